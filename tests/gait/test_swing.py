@@ -14,6 +14,7 @@ import mjx_climb as mc
 from mjx_climb.gait import schedule as gait
 from mjx_climb.gait import swing
 from mjx_climb.gait.swing import heights, swing_path
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.robot_import.load import load_robot
@@ -193,3 +194,15 @@ def test_tangents_through_low_reaction_swings(robots):
         difference = (plain(step * way) - plain(-step * way)) / (2 * step)
         np.testing.assert_allclose(slope, difference, rtol=1e-5)
         assert (np.abs(slope) > 1e-6 * np.abs(values[0])).all()
+
+
+@pytest.mark.parametrize("firm", [False, True])
+def test_a_swing_is_planned_for_feet_as_the_grips_hold_them(tmp_path, firm):
+    """Grips that transmit moments keep the attitude of a foot, where limbs have six joints."""
+    (tmp_path / "robot.xml").write_text(climbers.mjcf(3, 6))
+    data = climbers.config(tmp_path / "robot.xml", 3, 6)
+    change = {**LOW, "gait.stride": 0.04, "contact.rotational_stiffness": 5.0 if firm else 0.0}
+    scenario = mc.Scenario.model_validate(data).with_overrides(change)
+    path, robot = own_parameters(scenario).gait.swing_path, load_robot(scenario.robot)
+    np.testing.assert_array_equal(path, swing_path(scenario, robot, firm))
+    assert np.abs(path - swing_path(scenario, robot, not firm)).max() > 1e-6

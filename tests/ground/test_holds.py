@@ -597,6 +597,7 @@ BAD = {
         "VIEWPOINT: expected finite numbers, got 0",
     ),
     "size.pcd": (pcd_header("binary", "x y z", "4 4", "F F F", "1 1 1"), "size.pcd: SIZE: expected 3 words, got 4 4"),
+    "sign.pcd": (pcd_header("binary", "x y z", "4 -4 4", "F F F", "1 1 1"), "SIZE: expected whole numbers, 0 or above"),
     "gone.pcd": (pcd_header("binary_compressed", *XYZ), "gone.pcd: expected a whole file of points, got no points"),
     "back.pcd": (pcd_header("binary_compressed", *XYZ) + struct.pack("<2I", 3, 36) + b"\x20\7\7", "got damaged"),
     "less.pcd": (pcd_header("binary_compressed", *XYZ) + struct.pack("<2I", 2, 36) + b"\0a", "got 1 bytes of"),

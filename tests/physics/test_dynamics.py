@@ -36,6 +36,18 @@ def dynamics(state, tau, foot_force, push, cargo, engine, robot="hubrobo_v3_2"):
     return mc.forward_dynamics(state, tau, foot_force, push, cargo, gravity=GRAVITY, robot=robot, engine=engine)
 
 
+def test_whole_numbers_as_torques_are_those_numbers():
+    """The state decides about the precision."""
+    rng = np.random.default_rng(2)
+    with jax.enable_x64(True):
+        state = State(rng.normal(size=3), np.array([1.0, 0, 0, 0]), *rng.normal(size=(2, 3)), *rng.normal(size=(2, 12)))
+        feet = np.zeros((4, 3)), np.zeros(6), 0.0
+        whole, real = (dynamics(state, np.arange(12, dtype=kind), *feet, "limb") for kind in (int, float))
+    for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(real), strict=True):
+        np.testing.assert_array_equal(one, other)
+        assert one.dtype == np.float64
+
+
 def of_cases(part, name):
     return jnp.asarray([case[part][name] for case in CASES], float)
 

@@ -242,6 +242,19 @@ def test_as_many_steps_as_it_takes_end_at_the_target(pull):
     np.testing.assert_allclose(missed, np.linalg.norm(target - limb_frames(robot, None, few).foot, axis=-1))
 
 
+def test_a_foot_that_some_posture_within_the_limits_reaches_is_reached():
+    """Also one at a limit of its joints, which few starts reach: the others end short, less bent."""
+    robot, rng = HUBROBO, np.random.default_rng(11)
+    low, high = robot.joint_lower, robot.joint_upper
+    shares = np.clip(rng.uniform(-0.2, 1.2, (60, *low.shape)), 0.01, 0.99)
+    for share in shares:
+        goal = low + (high - low) * share
+        found = limb_joints(robot, limb_frames(robot, None, goal).foot)
+        assert found.errors.max() < 1e-6
+        np.testing.assert_allclose(limb_frames(robot, None, found.angles).foot, limb_frames(robot, None, goal).foot,
+                                   atol=1e-6)  # fmt: skip
+
+
 def test_of_several_postures_the_one_whose_knee_is_nearest_the_middle():
     """Of a limb of three: all postures by least squares from many starts, those within the limits ranked by hand."""
     robot, rng = HUBROBO, np.random.default_rng(7)

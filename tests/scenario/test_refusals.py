@@ -215,6 +215,7 @@ RULES = [
     ({"hardware": {"control_period": 0.0025}}, "control_period: expected a whole number of time steps of 0.001 s, "
      "or 0, got 0.0025"),
     (servo(rate=250.0), None),
+    (servo(rate=0.0), "hardware.servo.rate: expected a finite number above 0, or null, got 0"),
     (servo(rate=300.0), "hardware.servo.rate: expected a rate whose period is a whole number of time steps of 0.001 s"),
     (servo(rate=3000.0), "hardware.servo.rate: expected a rate whose period is a whole number of time steps of 0.001"),
     ({"hardware": {"command_delay": 0.5}}, None),

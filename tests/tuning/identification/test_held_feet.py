@@ -23,6 +23,17 @@ BOUNDS = {"position": 2e-4, "velocity": 5e-3, "effort": 0.2, "force": 0.02, "bas
           "base_orientation": 3e-5}  # fmt: skip
 
 
+@pytest.mark.parametrize("firm", [True, False])
+def test_grips_that_transmit_moments_hold_the_attitude_that_they_shut_in(firm):
+    scenario = mc.load_scenario("case_1_1", {"contact.rotational_stiffness": 5.0} if firm else {})
+    own = parameters(scenario)
+    hardware = hardware_of(own, stages_of(own, scenario.time_step, ROBOT), scenario.time_step, ROBOT)
+    pose, still = (ROBOT.stance_position, ROBOT.stance_orientation), jnp.zeros(3)
+    gripped = grips.gripped(ROBOT, hardware, State(*pose, still, still, ROBOT.stance_joints, jnp.zeros((4, 3))))
+    attitude = gripped.contact.attitude
+    assert (attitude.held.tolist() == [True] * 4) if firm else attitude is None
+
+
 @pytest.mark.parametrize(
     ("stiffness", "damping", "duration"),
     [

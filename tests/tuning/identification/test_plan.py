@@ -135,6 +135,11 @@ def test_of_limbs_that_are_alike_to_rounding_the_first_one_is_named(rig, free):
     assert free.used(targets, carried)[1] == "pull of LF"
 
 
+def test_a_log_tells_armature_frictions_and_the_command_delay_by_default():
+    servo = {f"hardware.servo.{name}" for name in ("armature", "coulomb_friction", "viscous_friction")}
+    assert {*Excitation().fit} == servo | {"hardware.command_delay"}
+
+
 def test_joints_whose_axis_is_upright_fall_neither_way(rig):
     assert rig.falling().tolist() == [[0.0, -1.0, 1.0]] * 4
 
@@ -302,6 +307,19 @@ def test_a_limit_that_holds_at_no_amplitude_is_told_in_one_line(rig):
     moved = np.full((4, 12), 0.1)
     with pytest.raises(ConfigError, match=r"expected limits that hold with a share of 0.7 of each, got .* at any"):
         excitation.within_limits(dataclasses.replace(rig, robot=low), {"a": [Segment("drop", 0, 4, 0.0, moved)]})
+
+
+def test_a_fall_that_uses_more_than_its_margin_is_refused_though_the_limits_hold(rig):
+    """It is not scaled: of a joint's way to its limit 0.85 are too much, 0.65 are not."""
+    room, moved = (rig.robot.joint_upper - rig.robot.stance_joints)[1, 0], np.zeros((300, 12))
+    for share in (0.65, 0.85):
+        moved[:, 3] = share * room * np.linspace(0, 1, 300)
+        made = {"a": [Segment("raise", 0, 300, 50.0, moved)]}
+        if share < 0.7:
+            assert excitation.within_limits(rig, made)[0][0].bound == ("joint limit of LH.coxa, 65 % of it",)
+            continue
+        with pytest.raises(ConfigError, match=r"joint limit of LH.coxa: expected .* a share of 0.7 .* got 0.85 of it"):
+            excitation.within_limits(rig, made)
 
 
 # --------------------------------------------------------------------------------------------------------- the result

@@ -19,10 +19,11 @@ class Curve:
     lower: float = -np.inf
     upper: float = np.inf
     calls: int = 0
+    sd: float = 100.0
 
     @property
     def whole_prior(self):
-        return Prior(np.zeros(2), np.full(2, 100.0), np.full(2, self.lower), np.full(2, self.upper))
+        return Prior(np.zeros(2), np.full(2, self.sd), np.full(2, self.lower), np.full(2, self.upper))
 
     free = fitted = np.full(2, True)
 
@@ -71,3 +72,11 @@ def test_a_search_whose_evaluations_run_out_says_so_and_a_model_that_diverges_gi
     slow = Curve(lambda x: np.exp(3 - x), lambda x: -np.diag(np.exp(3 - x)))
     assert ended(slow, (0.0, 0.0), most=2)[2] == "out of iterations"
     assert ended(Curve(lambda x: x * np.nan, lambda x: np.eye(2)), (0.0, 0.0)) is None
+
+
+@pytest.mark.parametrize("sd", [0.5, 5.0])
+def test_a_prior_pulls_by_its_standard_deviation(sd):
+    """Residuals 0.4 (x - 1) beside x / sd: the least squares are at 0.16 / (0.16 + 1 / sd^2), reached in few steps."""
+    curve = Curve(lambda x: 0.4 * (x - 1.0), lambda x: np.diag([0.4, 0.4]), sd=sd)
+    point, _, how = ended(curve, (0.5, 0.2))
+    assert how == "converged" and point == pytest.approx([0.16 / (0.16 + sd**-2)] * 2, rel=1e-3) and curve.calls < 12

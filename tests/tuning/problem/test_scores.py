@@ -137,6 +137,16 @@ def test_limits_are_those_of_the_scenario_the_settings_and_pd(name):
     ]
 
 
+def test_an_objective_of_another_length_than_the_members_is_refused():
+    pd = {"force_variation": np.array([2.0, 3.0, 4.0]), "base_deviation": np.ones(3), "travel": np.ones(3)}
+    assert objective(Search(), pd, lambda metrics: metrics["force_variation"] / 2).reference == 1.5
+    for own in (lambda metrics: metrics["force_variation"][:2], lambda metrics: metrics["force_variation"].mean()):
+        with pytest.raises(
+            mc.ConfigError, match=r"objective: expected an array made of metrics, shape \(3,\) as theirs"
+        ):
+            objective(Search(), pd, own)
+
+
 def test_a_search_is_settled_relative_to_its_best():
     """A thousandth of what it has, in any unit, not of 1; just what it asks for is enough."""
     for scale, better, done in ((1e-4, 0.9, False), (1e-4, 0.9995, True), (1e4, 0.9995, True), (-1.0, 1.0005, True)):
