@@ -182,20 +182,23 @@ def test_a_limb_has_as_many_numbers_as_the_longest_or_a_few_more(tmp_path, count
 def test_a_row_whose_date_there_is_not_is_left_out(tmp_path, date):
     names = [f"{joint}.position" for joint in JOINTS]
     dates = [f"2026-02-27T12:00:{0.5 * n:06.3f}Z" for n in range(50)]
-    rows = [[date if n == 10 else dates[n], *(f"{0.01 * n}" for _ in names)] for n in range(50)]
+    rows = [[date if n in (0, 10) else dates[n], *(f"{0.01 * n}" for _ in names)] for n in range(50)]
     (tmp_path / "log.csv").write_text("\n".join(",".join(row) for row in [["time", *names], *rows]))
     signal = read_log(tmp_path / "log.csv", ROBOT).signals["LF.coxa.position"]
-    there = np.delete(np.arange(50), 10)
-    np.testing.assert_allclose(signal.time, 0.5 * there, atol=1e-6)
+    there = np.delete(np.arange(50), [0, 10])
+    np.testing.assert_allclose(signal.time, 0.5 * (there - 1), atol=1e-6)
     np.testing.assert_allclose(signal.value, 0.01 * there)
 
 
 def test_a_column_of_words_is_none_of_names_for_a_motor_in_its_name(tmp_path):
-    names = [f"{joint}.position" for joint in JOINTS]
-    rows = [[f"{0.01 * n}", *(f"{0.001 * n}" for _ in names), ("run", "hold")[n % 2]] for n in range(50)]
-    (tmp_path / "log.csv").write_text("\n".join(",".join(row) for row in [["time", *names, "motor_mode"], *rows]))
-    log = read_log(tmp_path / "log.csv", ROBOT)
-    assert {len(log.signals[f"{joint}.position"].time) for joint in JOINTS} == {50}
+    """A row for each joint, whose name stands in a column behind another one of words."""
+    rows = [[f"{0.01 * n}", ("run", "hold")[n % 2], joint, f"{n + place}"]
+            for n in range(50) for place, joint in enumerate(JOINTS)]  # fmt: skip
+    head = ["time", "motor_mode", "joint", "position"]
+    (tmp_path / "log.csv").write_text("\n".join(",".join(row) for row in [head, *rows]))
+    signals = read_log(tmp_path / "log.csv", ROBOT).signals
+    for place, joint in enumerate(JOINTS):
+        np.testing.assert_array_equal(signals[f"{joint}.position"].value, np.arange(50) + place)
 
 
 def test_one_cell_that_packs_28_joints_with_stale_repeats(tmp_path):
