@@ -72,7 +72,7 @@ def main():
         for case in study.CASES:
             for row in rows_of(case, asked.members, asked.unseen):
                 print(row, flush=True)
-                write.writerow([f"{value:.4g}" if isinstance(value, float) else value for value in row])
+                write.writerow([f"{value:.5g}" if isinstance(value, float) else value for value in row])
 
 
 if __name__ == "__main__":
