@@ -3,7 +3,7 @@
     python docs/studies/known_grips.py results/grips.csv [--members 16] [--unseen 512]
 
 pd plans its targets from where its feet did grip. Their mean over some walks knows nothing of that, and is played to
-walks that took no part in it; so is each walk's own record, which checks the playing. `ceiling.md` has the table.
+walks that took no part in it; so is each walk's own record, which checks the playing. `ceiling.md` has the figures.
 """
 
 import argparse
@@ -28,9 +28,13 @@ HARDWARE = "dynamixel_x"
 COLUMNS = ("objective", "force_variation", "peak_foot_force", "lost")
 
 
-def parameters_of(scenario, draw):
-    """Return the parameters of a draw's walks, (N, ...), with pd's joint gains and gait."""
-    return plans.rows(scenario, PD(), {}, bounds.draws_of(scenario, draw, 0, {}).parameters, draw.members)
+def walked(scenario, draw, how):
+    """Return the parameters (N, ...) of a draw's walks under pd, and the targets (N, time, limb, joint) rad sent."""
+    drawn = bounds.draws_of(scenario, draw, 0, {}).parameters
+    parameters = plans.rows(scenario, PD(), {}, drawn, draw.members)
+    reached = plans.over_time(scenario, PD(), {}, parameters, **how).joint_targets
+    each = [plans.commanded(one, plans.row(parameters, n), scenario) for n, one in enumerate(reached)]
+    return parameters, np.stack(each)
 
 
 def rows_of(case, members, unseen):
@@ -42,13 +46,9 @@ def rows_of(case, members, unseen):
     others = ensembles.fresh(draw).model_copy(update={"members": unseen})
     (goal,) = searched.goals_on(plain, study.WEIGHTS, others)
     how = {"metrics": searched.TABLE, "engine": "limb", "dtype": np.float32}
-    seen, every = (parameters_of(scenario, each) for each in (draw, others))
-    (targets, also) = (plans.over_time(scenario, PD(), {}, each, **how).joint_targets for each in (seen, every))
+    _, sent = walked(scenario, draw, how)
+    every, back = walked(scenario, others, how)
     walks = plans.walks_of(scenario, goal, every, **how)
-    sent, back = (
-        np.stack([plans.commanded(one, plans.row(each, n), scenario) for n, one in enumerate(own)])
-        for own, each in ((targets, seen), (also, every))
-    )
     mean = np.broadcast_to(sent.mean(0), back.shape)
     feet = limb_frames(load_robot(scenario.robot), None, sent[:, :: scenario.steps // 200]).foot
     apart = 1e3 * float(np.sqrt(((feet - feet.mean(0)) ** 2).sum(-1).mean()))

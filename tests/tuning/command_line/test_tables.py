@@ -21,7 +21,7 @@ TABLES = {
     "empty": Table("", ["walk", *METRICS], [], 1),
 }
 RUNS = Table("", ["when", "folder", "differs in", "verdict"], [("", [[
-    "2026-11-30 03:15", "replay_23-seconds-and-nanoseconds", "log:/work/shared/cases/23-seconds-and-nanoseconds/a.bag",
+    "2026-11-30 03:15", "replay_23-seconds-and-nanoseconds", "log:/data/2026/logs/23-seconds-and-nanoseconds/a.bag",
     "goal (retuned_pd, kp 10.67, kd 0.32) not reached",
 ]])], 4)  # fmt: skip
 
