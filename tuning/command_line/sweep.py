@@ -160,6 +160,7 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
         with (
             shell.keeping(f"of {here} {unit}", folder, there),
             background(busy=1) as begin,
+            background() as apart,
             Gate() as gate,  # opened when the grid's program is traced: more traces at a time would wait for Python
         ):
 
@@ -181,15 +182,17 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
                     shell.say(f"{folder} is whole; {last} mjx-climb sweep --merge {shlex.quote(str(out))}")
                     shell.print_json(dumps({"shard": rows.shard.number, "of": rows.shard.count, unit: here}))
                     return
-            found = work.result(arrays)
+            found, alone = work.result(arrays), None
             if beside:
+                from tuning.comparisons import of_sweep
                 from tuning.pages import sweep as pages
 
+                alone = apart(lambda _: of_sweep.walk_alone(found))
                 with shell.stage("first map"):
                     first = pages.first(found, work.named())
                 if first is not None:
                     shell.first_result(found, first, again, pages.LACKS)
-            shell.result(found, again, None if begun is None else begun(ignore))
+            shell.result(found, again, None if begun is None else begun(ignore)._replace(alone=alone))
 
 
 @command("How does it depend on two gains?", "results/<config>-sweep", {"merge": merge})

@@ -39,17 +39,30 @@ GIVEN = "gains file"  # the name of a walk with gains that are not the config's
 PAPER = {(1.0, 1e4, 4e5), (1.0, 5e3, 5e4), (1.0, 5e3, 2e4)}
 
 
+class Walked(NamedTuple):
+    """A walk in double precision, and its metrics."""
+
+    walk: mc.Trajectory
+    metrics: Values
+
+
 class Begun(NamedTuple):
-    """The rivals of a grid, independent of its result: works that may begin before it has walked."""
+    """The rivals of a grid, as works that go on before it is compared with them."""
 
     rival: Work[retuned_pd.Rival | None]  # pd retuned
     limit: Work[xr.DataArray]  # of stability
+    alone: Work[dict[str, Walked]] | None = None  # `walk_alone`, which the grid's result decides about
 
 
 def begin(problem: Problem, walked: Problem, axes: Axes, start: Begin) -> Begun:
-    """Begin the rivals of a grid with `axes` as of `tuning.sweep`; `walked` has the gains of the grid."""
+    """Begin what does not depend on the result of a grid with `axes` as of `tuning.sweep`, whose gains `walked` has."""
     limit = start(lambda _: stability_limit.over_axes(walked.scenario, axes, law=walked.law, engine=problem.engine))
     return Begun(start(lambda _: retuned_pd.least(problem.scenario, halvings=1, engine=problem.engine)), limit)
+
+
+def walk_alone(found: Swept) -> dict[str, Walked]:
+    """Simulate the best of a grid, gains that were given beside it, the scenario's own and pd, by name."""
+    return _walked(found.problem, _walkers(found))
 
 
 def own_name(problem: Problem) -> str:
@@ -92,42 +105,42 @@ def compare(
         found: the grid.
         stage: opened for each longer work.
         begun: the result of `begin`, where it was begun before the grid walked.
-        draw: called with the grid and the rows that it can be drawn with, while pd is retuned.
+        draw: called with the grid and the rows that it can be drawn with, while pd retuned walks.
     """
     problem, walked, own, best = found.problem, found.walked, own_name(found.problem), best_cell(found.data)
     axes = {name: found.data[name].values for name in found.axes}
     large = found.data["diverged"].size > HISTORIES
-    alone = _Alone(problem, ("best", retuned_pd.NAME, retuned_pd.UNSEARCHED, GIVEN, own, "pd"))
     with background() as beside:
         others = begun or begin(problem, walked, axes, beside)
         walking_again = beside(lambda _: with_histories(found.data, walked, best)) if large else None
-        walkers: dict[str, Walker] = {"pd": (under_pd(problem.scenario), None), own: (problem.scenario, problem.law)}
-        walkers |= {} if found.gains is None else {GIVEN: (walked.scenario, walked.law)}
-        if best is not None:
-            at_best = walked.with_gains({name: best[name].item() for name in found.axes})
-            walkers["best"] = at_best.scenario, at_best.law
         with stage("walks alone"):
-            alone.walk(walkers)
-        with stage("stability limit"):
-            data = found.data.assign(spectral_radius=stability_limit.on_map(others.limit(ignore), found.data))
-        drawn = draw(data, alone.rows(found.axes))
-        level = None
-        with stage("pd retuned"):
+            alone = walk_alone(found) if others.alone is None else others.alone(ignore)
+
+        def walk_retuned() -> tuple[retuned_pd.Rival | None, dict[str, Walked], AtOneStep | None]:
             rival = others.rival(ignore)
             if best is not None and (rival is None or (rival.lacks and best[VARIATION] < rival.value)):
                 rival = retuned_pd.least(problem.scenario, engine=problem.engine)  # a verdict takes all of pd's bounds
-            if rival is not None:
-                rivals = beside_retuned(problem, rival.joint, walkers.get("best"))
-                own_step = rivals[retuned_pd.NAME][0].time_step
-                level = None if own_step == problem.scenario.time_step else AtOneStep(own_step, np.nan)
-                alone.walk(rivals)
+            if rival is None:
+                return None, {}, None
+            rivals = beside_retuned(problem, rival.joint, _walkers(found).get("best"))
+            own_step = rivals[retuned_pd.NAME][0].time_step
+            level = None if own_step == problem.scenario.time_step else AtOneStep(own_step, np.nan)
+            return rival, _walked(problem, rivals), level
+
+        retuned = beside(lambda _: walk_retuned())
+        with stage("stability limit"):
+            data = found.data.assign(spectral_radius=stability_limit.on_map(others.limit(ignore), found.data))
+        drawn = draw(data, _rows(alone, own, found.axes))
+        with stage("pd retuned"):
+            rival, rivals, level = retuned(ignore)
         histories = found.data
         if walking_again is not None:
             with stage("histories"):
                 histories = walking_again(ignore)
-    rows = alone.rows(found.axes)
-    worth, level, said = conclusions(found, best, rows, rival, level, alone.metrics.get(LEVEL))
-    walks = {name: alone.walks[name] for name in rows}
+    rows = _rows(alone | rivals, own, found.axes)
+    at_step = rivals[LEVEL].metrics if LEVEL in rivals else None
+    worth, level, said = conclusions(found, best, rows, rival, level, at_step)
+    walks = {name: (alone | rivals)[name].walk for name in rows}
     remedied = []
     if best is None:
         with stage("what would help", compiles=False):
@@ -138,38 +151,44 @@ def compare(
     )
 
 
-class _Alone:
-    """Walks beside a grid, and their metrics, by name."""
+def _walkers(found: Swept) -> dict[str, Walker]:
+    """Return who walks beside a grid, but for the rivals that are searched."""
+    problem, walked, best = found.problem, found.walked, best_cell(found.data)
+    walkers: dict[str, Walker] = {"pd": (under_pd(problem.scenario), None)}
+    walkers[own_name(problem)] = problem.scenario, problem.law
+    if found.gains is not None:
+        walkers[GIVEN] = walked.scenario, walked.law
+    if best is not None:
+        at_best = walked.with_gains({name: best[name].item() for name in found.axes})
+        walkers["best"] = at_best.scenario, at_best.law
+    return walkers
 
-    def __init__(self, problem: Problem, order: Sequence[str]) -> None:
-        self._problem, self._order = problem, order  # of the rows
-        self.walks: dict[str, mc.Trajectory] = {}
-        self.metrics: dict[str, Values] = {}
 
-    def walk(self, walkers: Mapping[str, Walker]) -> None:
-        """Simulate robots side by side: most of the time goes to the compiler, where each has a program of its own."""
-        with ThreadPoolExecutor(devices.usable_cores()) as pool:
+def _walked(problem: Problem, walkers: Mapping[str, Walker]) -> dict[str, Walked]:
+    """Simulate robots side by side: most of the time goes to the compiler, where each has a program of its own."""
+    with ThreadPoolExecutor(devices.usable_cores()) as pool:
 
-            def measured(work: Work[mc.Trajectory]) -> tuple[mc.Trajectory, Values]:
-                walk = work(ignore)
-                return walk, mc.metrics(walk, self._problem.metrics)
+        def measured(work: Work[mc.Trajectory]) -> Walked:
+            walk = work(ignore)
+            return Walked(walk, mc.metrics(walk, problem.metrics))
 
-            def start(work: Work[Any]) -> Work[Any]:
-                future = pool.submit(measured, work)
-                return lambda _: future.result()
+        def start(work: Work[Any]) -> Work[Any]:
+            future = pool.submit(measured, work)
+            return lambda _: future.result()
 
-            both: dict[str, Any] = walks_together(self._problem, walkers, start)
-            for name, each in both.items():
-                self.walks[name], self.metrics[name] = each(ignore)
+        both: dict[str, Any] = walks_together(problem, walkers, start)
+        return {name: each(ignore) for name, each in both.items()}
 
-    def rows(self, axes: Sequence[str]) -> dict[str, tuple[Values | None, Values]]:
-        """Return the gains, and values at paths among the axes of a grid, and the metrics of these walks."""
-        paths, found = [name for name in axes if is_path(name)], dict[str, tuple[Values | None, Values]]()
-        for name in (name for name in self._order if name in self.walks):
-            walk = self.walks[name]
-            gains, there = gains_of(walk), {path: walk.parameters.at(path) for path in paths}
-            found[name] = {**(gains or {}), **there} if there else gains, self.metrics[name]
-        return found
+
+def _rows(walked: Mapping[str, Walked], own: str, axes: Sequence[str]) -> dict[str, tuple[Values | None, Values]]:
+    """Return the gains, and values at paths among the axes of a grid, and the metrics of walks beside it."""
+    paths, found = [name for name in axes if is_path(name)], dict[str, tuple[Values | None, Values]]()
+    order = ("best", retuned_pd.NAME, retuned_pd.UNSEARCHED, GIVEN, own, "pd")
+    for name in (name for name in order if name in walked):
+        walk, metrics = walked[name]
+        gains, there = gains_of(walk), {path: walk.parameters.at(path) for path in paths}
+        found[name] = {**(gains or {}), **there} if there else gains, metrics
+    return found
 
 
 def conclusions(

@@ -364,5 +364,6 @@ def hypercube(rng: np.random.Generator, count: int, lower: np.ndarray, upper: Ar
 def worst_mean(values: Any, share: float, *, larger_is_better: bool = False) -> Any:
     """Return the mean over the worst members (axis 0), the conditional value at risk: (members, ...) -> (...)."""
     count = max(1, math.ceil(share * values.shape[0] - 1e-9))
-    ordered = namespace(values).sort(values, axis=0)
-    return (ordered[:count] if larger_is_better else ordered[-count:]).mean(0)
+    # NumPy sorts rows in half the time of columns
+    ordered = namespace(values).sort(values.T.copy(), axis=-1).T
+    return (ordered[:count] if larger_is_better else ordered[-count:]).copy().mean(0)

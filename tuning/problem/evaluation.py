@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 from collections.abc import Hashable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -30,7 +29,6 @@ from tuning.problem.spaces import NO_SPACE, Space, to_gains64
 # Directions above which derivatives are taken in reverse mode: a tangent costs some 0.4 values on a CPU and 0.65 on an
 # H200, reverse mode of two sums some ten; `doctor --bench` measures where they meet. All gains with axes stay below.
 REVERSE_ABOVE = 24
-_SORTED = 2**13  # walks, at least, that are scored by one thread
 RIGID = 1e12  # kg, kg m^2: a virtual mass that no wrench moves, with which base admittance is pd
 
 
@@ -146,18 +144,9 @@ class Problem:
 
 def report_of(objective: Goal, metrics: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Return the fields of an `Evaluation` of points without derivatives, by their metrics (B,) or (members, B)."""
-    if not isinstance(objective, Objective) or objective.function is not None:
-        report: dict[str, Any] = _compiled_scored(objective, metrics)[1]
-        return report
-    if objective.worst is None:
-        return _scored(objective, metrics)[1]
-    # NumPy sorts members in a tenth of XLA's time, and threads of it some points each
-    members, points = metrics["diverged"].shape
-    each = max(_SORTED // members, -(-points // devices.usable_cores()))
-    parts = [slice(start, start + each) for start in range(0, points, each)]
-    with ThreadPoolExecutor(len(parts)) as threads:
-        found = threads.map(lambda part: _scored(objective, {n: v[:, part] for n, v in metrics.items()})[1], parts)
-        report = jax.tree.map(lambda *some: np.concatenate(some), *found)
+    # NumPy sorts members in a tenth of XLA's time, and one thread in less than several, which wait for Python
+    by_numpy = isinstance(objective, Objective) and objective.function is None
+    report: dict[str, Any] = (_scored if by_numpy else _compiled_scored)(objective, metrics)[1]
     return report
 
 

@@ -363,7 +363,7 @@ def test_an_interrupted_search_goes_on_with_the_same_result(scenario, ensemble, 
 
 @pytest.mark.nightly
 @pytest.mark.slow
-def test_gradients_of_the_robust_objective(ensemble):
+def test_gradients_of_the_robust_objective(scenario, ensemble):
     """Forward derivatives through all members and the worst of them agree with central differences."""
     settings = search.Search.make({"weights": {"force_variation": 1.0, "peak_pull_force": 1.0}, "precision": "float64"})
     problem = tune.problem_of(scenario, settings, ensemble=ensemble)
