@@ -150,10 +150,10 @@ def plot_schedule(table: xr.Dataset) -> Figure:
             for some, fill in ((feasible, color), (~feasible, "white")) if marked else ():
                 panel.plot(gravity[some], values[some], "o", color=color, ms=3, mfc=fill)
     for panel in panels:  # a decade at least: less would make mountains of small differences
-        panel.set_yscale("log")
-        low, high = panel.get_ylim()
-        room = max(np.sqrt(10 * low / high), 1.0)
+        low, high = panel.dataLim.intervaly
+        room = max(np.sqrt(10 * low / high), (high / low) ** 0.05)
         panel.set_ylim(low / room, high * room)
+        panel.set_yscale("log")
         plain_numbers(panel.yaxis, few=high * room**2 / low < 1e3)
     below.axhline(100, color="0.6", linewidth=0.8)
     below.set(ylabel="force variation\n[% of pd]", xscale="log", xlabel="gravity [G]")

@@ -64,6 +64,15 @@ def test_words_and_numbers_of_a_schedule_do_not_collide(gravity, spread):
     assert all(label.get_window_extent().y0 >= 0 for label in labels)
 
 
+@pytest.mark.parametrize("gain", [40.0, 1e4])
+def test_gains_that_are_equal_but_for_rounding_have_a_decade(gain):
+    table = schedule_over([1 / 6, 1.0])
+    table["damping"] = xr.full_like(table["damping"], gain)
+    table["damping"][0] = np.nextafter(gain, 2 * gain)
+    _, damping, _ = plot_schedule(table).axes
+    np.testing.assert_allclose(damping.get_ylim(), gain * np.sqrt([0.1, 10]))
+
+
 def test_the_whole_front_of_pd_is_on_the_picture_of_a_front():
     against, better = np.array([1e-3, 2e-3, 4e-3]), np.array([90.0, 60.0, 50.0])
     data = {
