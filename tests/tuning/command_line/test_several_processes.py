@@ -219,7 +219,8 @@ def test_judged_in_shards_is_the_same_file(tmp_path):
     gains.write_text("inertia: 2.0\ndamping: 30.0\nstiffness: 500.0\n")
     judge = ["evaluate", *SHORT, "--gains", gains, "--members", "72"]
     alone = json.loads(finish(*judge, "--out", one, "--json")[0])
-    assert list(alone) == ["mine", "config", "pd"] and 0 < alone["pd"]["mean"]["force_variation"]
+    judged = alone["gains"]
+    assert list(judged) == ["mine", "config", "pd"] and 0 < judged["pd"]["mean"]["force_variation"]
     for number in (1, 2, 3):
         finish(*judge, "--out", three, "--shard", f"{number}/3")
     assert "; 24 are there already" in finish(*judge, "--out", three, "--shard", "2/3")[1]
