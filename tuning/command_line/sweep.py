@@ -184,10 +184,13 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
                     return
             found, alone = work.result(arrays), None
             if beside:
+                from mjx_climb.execution import devices
                 from tuning.comparisons import of_sweep
                 from tuning.pages import sweep as pages
 
-                alone = apart(lambda _: of_sweep.walk_alone(found))
+                # with two cores the traces of their programs would keep the first map waiting
+                if devices.usable_cores() > 2:
+                    alone = apart(lambda _: of_sweep.walk_alone(found))
                 with shell.stage("first map"):
                     first = pages.first(found, work.named())
                 if first is not None:

@@ -17,6 +17,7 @@ import pytest
 import typer
 
 import mjx_climb as mc
+from mjx_climb.execution import devices
 from mjx_climb.viz.rendering import RenderingError
 from tests import approved
 from tests.shell import ROOT
@@ -390,6 +391,7 @@ def traced(monkeypatch, tmp_path, folder):
         return loaded[key]
 
     monkeypatch.setattr(mc, "load_scenario", load_once)
+    monkeypatch.setattr(devices, "usable_cores", lambda: 4)
 
     def run(line):
         calls.reset_mock()
