@@ -445,7 +445,7 @@ def test_a_sweep_that_is_stopped_after_its_first_map_leaves_it(call, monkeypatch
 
     monkeypatch.setattr(Rows, "walk", lambda *_: values)
     monkeypatch.setattr(sweeps.Grid, "named", lambda _: {"config": pd, "pd": pd})
-    monkeypatch.setattr(of_sweep, "begin", lambda *_: None)
+    monkeypatch.setattr(of_sweep, "begin", lambda *_: of_sweep.Begun(None, None))
     monkeypatch.setattr("tuning.pages.sweep.compare", stopped)
     code, out, err = call("sweep", CONFIG, *SHORT, *GRID, "--out", tmp_path)
     assert code == 130
