@@ -334,7 +334,7 @@ def test_engine_and_batch_size_reach_the_rollouts(command, engine, files, monkey
 
     for name in ("rollout", "rollout_metrics", "rollout_histories"):
         monkeypatch.setattr(mc, name, rollout)
-    monkeypatch.setattr(of_sweep, "begin", lambda *_: None)
+    monkeypatch.setattr(of_sweep, "begin", lambda *_: of_sweep.Begun(None, None))
     name, *options = command.format(files=files).split()
     with pytest.raises(_Called):
         main([name, CONFIG, *options, "--engine", engine, "--out", str(tmp_path / "out")])
@@ -499,7 +499,7 @@ def test_a_long_sweep_says_before_how_long_it_takes(count, said, monkeypatch, ca
         raise _Called
 
     monkeypatch.setattr(devices, "usable_cores", lambda: 2)
-    monkeypatch.setattr(of_sweep, "begin", lambda *_: None)
+    monkeypatch.setattr(of_sweep, "begin", lambda *_: of_sweep.Begun(None, None))
     monkeypatch.setattr(Rows, "walk", walk)
     monkeypatch.setattr(jax, "devices", lambda *_: jax.local_devices(backend="cpu"))
     with pytest.raises(_Called):
