@@ -188,7 +188,7 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
                 from tuning.comparisons import of_sweep
                 from tuning.pages import sweep as pages
 
-                # with two cores the traces of their programs would keep the first map waiting
+                # on two cores the first map would wait while the programs of these walks are traced
                 if devices.usable_cores() > 2:
                     alone = apart(lambda _: of_sweep.walk_alone(found))
                 with shell.stage("first map"):

@@ -137,10 +137,11 @@ def compare(
         if walking_again is not None:
             with stage("histories"):
                 histories = walking_again(ignore)
-    rows = _rows(alone | rivals, own, found.axes)
+    every = alone | rivals
+    rows = _rows(every, own, found.axes)
     at_step = rivals[LEVEL].metrics if LEVEL in rivals else None
     worth, level, said = conclusions(found, best, rows, rival, level, at_step)
-    walks = {name: (alone | rivals)[name].walk for name in rows}
+    walks = {name: every[name].walk for name in rows}
     remedied = []
     if best is None:
         with stage("what would help", compiles=False):

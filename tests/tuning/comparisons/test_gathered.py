@@ -220,9 +220,8 @@ def test_rivals_of_a_grid_that_were_begun_before_it_are_not_begun_again(walks, r
     alone, walked = of_sweep.walk_alone(swept), len(walks)
     again = of_sweep.compare(swept, begun=begun._replace(alone=lambda _: alone))
     assert [*alone] == ["pd", "paper", "best"] and [*again.rows] == [*found.rows] and again.verdict == found.verdict
-    assert (
-        all(again.walks[name] is alone[name].walk for name in alone) and len(walks) - walked == 2
-    )  # pd retuned, planned
+    assert all(again.walks[name] is alone[name].walk for name in alone)
+    assert len(walks) - walked == 2  # pd retuned, planned
     problem, works = swept.problem, []
     of_sweep.begin(problem, dataclasses.replace(problem, law=PD()), {"kp": np.array([1.0])}, works.append)
     assert len(works) == 2 and not rivals
