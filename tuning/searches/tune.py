@@ -37,6 +37,9 @@ from tuning.problem.search import METHODS, OWN_METHOD, ROBUST_WEIGHTS, Judge, Se
 from tuning.problem.spaces import JOINT, to_gains64
 from tuning.results.tuned import CHECKED, Robust, Tuned, from_rounds, of_seeds
 
+FINALISTS = 8  # points at least that are checked, the scenario's own gains among them
+NEAR = 0.02  # root mean square difference, relative to the bounds' widths, below which two points are one finalist
+
 OwnMethod = str | Method | type[Method] | Callable[[Task], Points]  # a method, or the name of one
 
 
@@ -263,43 +266,55 @@ def run(
     method = method or method_of(search.method)
     more = {} if patience is None else {"patience": patience}
     own, interrupted = functools.partial(search_identity, problem, search, **more), False
-    last: Request | None = None
+    first: Request | None = None
     checks = problem.ensemble is not None and not isinstance(problem.own_objective, Goal)
     in_all = method.rounds(task)
     with Rounds(in_all + checks if in_all else 0, out, own, progress) as rounds:
 
         def evaluate(request: Request) -> Evaluation:
-            nonlocal last
-            last = request
+            nonlocal first
+            first = first or request
             return rounds.evaluate(problem, request)
 
         def enough() -> bool:
             return patience is not None and settled(rounds.evaluated["value"] + rounds.evaluated["penalty"], patience)
 
         try:
-            ended = follow(points, evaluate, enough)
-            if checks and last is not None:
+            ended = follow(points, evaluate, enough) or rounds.done < in_all
+            if checks and first is not None:
                 assert problem.ensemble is not None
                 apart = redrawn(problem, search, ensembles.fresh(problem.ensemble, ensembles.Use.CHECK))
-                rounds.evaluate(apart, finalists(last, rounds.evaluated, start))
+                asked = finalists(problem.space, first, rounds.evaluated, start)
+                rounds.in_all = in_all and rounds.done + len(asked)
+                for request in asked:
+                    rounds.evaluate(apart, request)
         except KeyboardInterrupt:
             if not rounds.done:
                 raise
             interrupted = True
     found = from_rounds(problem, search, rounds.evaluated, interrupted=interrupted)
     if patience is not None:
-        found.data.attrs["converged"] = int(not interrupted and (ended or rounds.done < rounds.in_all))
+        found.data.attrs["converged"] = int(not interrupted and ended)
     return found
 
 
-def finalists(last: Request, evaluated: Mapping[str, np.ndarray], start: np.ndarray) -> Request:
-    """Return the start and the best of other points, as the last round asked: no other program is compiled for them."""
+def finalists(
+    space: spaces.Space, first: Request, evaluated: Mapping[str, np.ndarray], start: np.ndarray
+) -> list[Request]:
+    """Return the start and the best of other points that lie apart, in rounds as the first: no new program is compiled.
+
+    Neighbours fare alike: where the best breaks a limit on other walks, so do those beside it.
+    """
     theta, merit = evaluated["theta"], evaluated["value"] + evaluated["penalty"]
     ranked = theta[np.argsort(np.where(np.isfinite(merit), merit, np.inf), kind="stable")]
-    _, first = np.unique(ranked, axis=0, return_index=True)
-    others = [each for each in ranked[np.sort(first)] if not np.array_equal(each, start)]
-    size = len(last.theta)
-    return Request(np.resize([start, *others[: size - 1]], (size, start.size)), last.directions, CHECKED)
+    ranked, chosen, size = ranked[(ranked != start).any(1)], [start], len(first.theta)
+    rounds = math.ceil(FINALISTS / size)
+    while len(ranked) and len(chosen) < rounds * size:
+        chosen.append(ranked[0])
+        away = ((ranked - ranked[0]) / (space.upper - space.lower)) ** 2
+        ranked = ranked[away.mean(1) > NEAR**2]
+    points = np.resize(chosen, (rounds, size, start.size))
+    return [Request(each, first.directions, CHECKED) for each in points]
 
 
 def _for_this_machine(search: Search, space: spaces.Space) -> Search:

@@ -259,15 +259,26 @@ def test_the_best_on_walks_that_no_search_has_seen_is_the_result():
     assert tuned.best_of(arrays | {"phase": phases, "feasible": [True, True, True, False, True]}) == 4
 
 
-def test_start_and_best_points_are_checked():
-    theta = np.array([[0.0], [1.0], [2.0], [2.0], [3.0], [0.0]])
-    evaluated = {"theta": theta, "value": np.array([0.5, 0.4, 0.2, 0.2, np.nan, 0.1]), "penalty": np.zeros(6)}
-    last = Request(np.zeros((3, 1)), np.ones((1, 1)), "population")
-    asked = finalists(last, evaluated, np.zeros(1))
-    assert asked.theta.tolist() == [[0.0], [2.0], [1.0]] and asked.phase == tuned.CHECKED
-    assert asked.directions is last.directions
-    few = finalists(Request(np.zeros((8, 1)), None, ""), {name: each[:2] for name, each in evaluated.items()}, theta[0])
-    assert few.theta[:, 0].tolist() == [0, 1, 0, 1, 0, 1, 0, 1]
+def box(size, width=1.0):
+    lower, units = np.zeros(size), np.zeros(size)
+    return spaces.Space(tuple(map(str, range(size))), lower, lower + width, units, {}, np.zeros(0))
+
+
+def test_start_and_best_points_that_lie_apart_are_checked():
+    theta = np.array([[0.0], [1.0], [2.0], [2.0], [2.01], [3.0], [0.0]])
+    evaluated = {"theta": theta, "value": np.array([0.5, 0.4, 0.2, 0.2, 0.3, np.nan, 0.1]), "penalty": np.zeros(7)}
+    first = Request(np.zeros((3, 1)), np.ones((1, 1)), "random points")
+    asked = finalists(box(1), first, evaluated, np.zeros(1))
+    assert [each.theta[:, 0].tolist() for each in asked] == [[0, 2, 1], [3, 0, 2], [1, 3, 0]]
+    assert all(each.phase == tuned.CHECKED and each.directions is first.directions for each in asked)
+    assert finalists(box(1, 0.4), first, evaluated, np.zeros(1))[0].theta[:, 0].tolist() == [0, 2, 2.01]
+
+
+def test_a_search_that_ends_with_one_point_a_round_checks_others_than_its_start():
+    """Descents end so: the start alone would be checked, and be the result whatever was found."""
+    evaluated = {"theta": np.array([[0.0], [1.0]]), "value": np.array([1.0, 0.5]), "penalty": np.zeros(2)}
+    asked = finalists(box(1), Request(np.zeros((1, 1)), np.eye(1), "winner alone"), evaluated, np.zeros(1))
+    assert [each.theta.item() for each in asked] == [0, 1] * 4
 
 
 def test_each_use_and_each_search_has_walks_of_its_own(ensemble):
@@ -282,8 +293,8 @@ def test_search_and_judgement(scenario):
     late = {"force_delay": (0.002, 0.005)}
     ensemble = Ensemble.make({"members": 4, "pushes": SHORT_PUSHES, "cargo": {"start": (0.0, 0.1)}, "hardware": late})
     found = tuning.robust(scenario, ensemble, method="cmaes", starts=4, iterations=2)
-    assert found.data["phase"].values.tolist() == ["first points"] * 4 + ["population"] * 4 + [tuned.CHECKED] * 4
-    assert found.env_steps == 12 * ensemble.members * scenario.steps
+    assert found.data["phase"].values.tolist() == ["first points"] * 4 + ["population"] * 4 + [tuned.CHECKED] * 8
+    assert found.env_steps == 16 * ensemble.members * scenario.steps
     assert found.gains.kp is not None
     paper, calm = mc.Gains(1.0, 5e3, 2e4), {"kp": 30.0, "kd": 0.5}
     rivals = {"robust": found.gains, "config": paper}

@@ -95,20 +95,26 @@ def test_before_a_point_keeps_the_limits_there_is_no_best():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_points_that_are_checked_are_the_start_and_the_best_others(seed):
-    """Each once, those that diverged last; repeated where there are fewer than the last round had."""
+    """Each once and none beside a better one, those that diverged last; repeated where they do not fill the rounds."""
     rng = np.random.default_rng(seed)
     theta = rng.integers(0, 4, (12, 2)).astype(float)
     value, penalty = theta @ [1.0, 0.3] + 0.01 * rng.integers(0, 3, 12), np.zeros(12)
     value[rng.integers(0, 12, 2)] = np.nan
     start, size = theta[3], int(rng.integers(1, 15))
     ranked, others = sorted(range(12), key=lambda n: (math.inf if np.isnan(value[n]) else value[n], n)), []
+    width = np.array([10.0, 1.5 / tune.NEAR])
+    space = spaces.Space(("a", "b"), np.zeros(2), width, np.zeros(2), {}, np.zeros(0))
     for n in ranked:
-        if theta[n].tolist() not in [start.tolist(), *others]:
-            others.append(theta[n].tolist())
-    wanted = list(itertools.islice(itertools.cycle([start.tolist(), *others[: size - 1]]), size))
-    last = Request(np.zeros((size, 2)), np.eye(2), "last")
-    found = tune.finalists(last, {"theta": theta, "value": value, "penalty": penalty}, start)
-    assert found.theta.tolist() == wanted and found.directions is last.directions and found.phase != "last"
+        apart = [math.dist(theta[n] / width, each / width) / math.sqrt(2) for each in others]
+        if (theta[n] != start).any() and all(each > tune.NEAR for each in apart):
+            others.append(theta[n])
+    rounds = next(count for count in itertools.count(1) if count * size >= tune.FINALISTS)
+    wanted = list(itertools.islice(itertools.cycle([start, *others[: rounds * size - 1]]), rounds * size))
+    first = Request(np.zeros((size, 2)), np.eye(2), "first")
+    found = tune.finalists(space, first, {"theta": theta, "value": value, "penalty": penalty}, start)
+    assert np.concatenate([each.theta for each in found]).tolist() == np.array(wanted).tolist()
+    for each in found:
+        assert each.directions is first.directions and each.phase != "first" and len(each.theta) == size
 
 
 def test_seeds_search_one_after_the_other_in_folders_of_their_own(monkeypatch, tmp_path):
