@@ -139,12 +139,15 @@ def _with(found: Any, given: Mapping[str, Any], place: str, source: str) -> Comp
     except ConfigError as error:
         raise error.moved(key=f"{place}.{error.key}") from None
     changed = section.model_dump(exclude_unset=True)
+    changed |= {name: _array(changed[name]).astype(float) for name in made.VALUES if name in changed}
     try:
-        changed |= {name: _array(changed[name]).astype(float) for name in made.VALUES if name in changed}
         component: Component = found(**changed) if isinstance(found, type) else dataclasses.replace(found, **changed)
+    except (TypeError, ValueError) as error:  # of its own checks
+        raise ConfigError(source, place, reason=str(error).partition("\n")[0] or type(error).__name__) from None
+    try:
         component = with_values(component, {}, name=place)
-    except (TypeError, ValueError) as error:
-        raise ConfigError(source, reason=str(error).splitlines()[0]) from None
+    except ValueError as error:
+        raise ConfigError(source, reason=str(error)) from None
     for name, field in made.VALUES.items():
         if np.ndim(getattr(component, name)) > len(field.shape):
             shape = np.shape(getattr(component, name))

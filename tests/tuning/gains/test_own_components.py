@@ -45,6 +45,20 @@ class Driveless(mc.Actuator):
 
 class Calm(mc.Disturbance):
     pass
+
+
+class Picky(mc.Disturbance):
+    reason = "a wind needs a speed\\nand a direction",
+
+    def __post_init__(self):
+        raise ValueError(*self.reason)
+
+    def act(self, time, body):
+        return body.untouched()
+
+
+class Speechless(Picky):
+    reason = ()
 """
 SHORT = ["duration=0.3", "control.controller=pd"]
 ROWS = {"normals": [[0.0, 0.0, -1.0], [1.0, 0.0, 0.0]], "limits": [15.0, 8.0]}
@@ -188,6 +202,8 @@ def test_what_a_component_cannot_take_is_refused_in_one_line(changes, said):
             "{file}:Calm",
             "{file}: expected Calm to have every method of mjx_climb.Disturbance, got none named act",
         ),
+        ("--disturbance", "{file}:Picky", "case_1_2.yaml: disturbance.others.0: a wind needs a speed"),
+        ("--disturbance", "{file}:Speechless", "case_1_2.yaml: disturbance.others.0: ValueError"),
     ],
 )
 def test_a_bad_name_or_class_at_the_shell_is_one_line(file, call, tmp_path, option, text, said):
