@@ -251,11 +251,11 @@ def test_the_command_writes_table_page_data_and_gains(shell, scenario):
     told = json.loads((folder / "summary.json").read_text())
     names = ["base_admittance", "Shared", "PlannedTransfer", "retuned_pd"]
     assert list(told["laws"]) == names
-    assert {own["points"] for own in told["laws"].values()} == {12}
+    assert {own["points"] for own in told["laws"].values()} == {16}
     searches = {
         (each["seed"], each["points"], each["converged"]) for law in names for each in told["laws"][law]["seeds"]
     }
-    assert searches == {(0, 12, False), (1, 12, False)}
+    assert searches == {(0, 16, False), (1, 16, False)}
     assert told["verdict"].endswith(f"not every search of {', '.join(names)} had converged")
     assert [own["reads_forces"] for own in told["laws"].values()] == [True, True, False, False]
     page = html.unescape((folder / "report.html").read_text())
