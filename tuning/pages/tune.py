@@ -28,7 +28,7 @@ from tuning.pages.margins import plot_margins
 from tuning.pages.page import Findings, Page, Table
 from tuning.problem.spaces import kind_of
 from tuning.results.swept import axes_of
-from tuning.results.tuned import AGREEMENT, Tuned
+from tuning.results.tuned import AGREEMENT, CHECKED, Tuned
 
 CONVERGENCE = "How the search converged."
 WALKS = "The tuned gains beside pd over time: red crosses mark a torn gripper, shading a disturbance."
@@ -153,17 +153,25 @@ def _points_of_map(found: Tuned, over: xr.Dataset, baseline: Values) -> dict[str
 
 @plots.style()
 def plot_convergence(found: Tuned) -> Figure:
-    """Draw the objective over the env-steps spent: every feasible point, the best so far, and gradient norms."""
+    """Draw the objective over the env-steps spent: every feasible point, the best so far, and gradient norms.
+
+    Of a search over an ensemble, the points that were checked on other walks, and the result among them.
+    """
     history = found.data
     spent = history["env_steps"].values / 1e6
     value = np.where(history["feasible"], history["value"], np.nan)
-    norm = history["gradient_norm"].values
+    norm, checked = history["gradient_norm"].values, history["phase"].values == CHECKED
     with_gradient = np.isfinite(norm).any()
     figure = Figure(figsize=(plots.COLUMN, 3.2 if with_gradient else 2.2), layout="constrained")
     axes = figure.subplots(1 + with_gradient, 1, sharex=True, squeeze=False)[:, 0]
-    axes[0].plot(spent, value, ".", color="0.65", markersize=2.5, label="judged, keeps every limit")
+    axes[0].plot(spent[~checked], value[~checked], ".", color="0.65", markersize=2.5, label="keeps every limit")
+    if checked.any():
+        axes[0].plot(
+            spent[checked], value[checked], "_", color=plots.PURPLE, markersize=4, label="on the check's walks"
+        )
+        axes[0].plot(spent[found.best], value[found.best], "*", color="0.1", markersize=5, label="result")
     if np.isfinite(value).any():
-        axes[0].plot(spent, np.fmin.accumulate(value), color=plots.BLUE, label="best so far")
+        axes[0].plot(spent[~checked], np.fmin.accumulate(value[~checked]), color=plots.BLUE, label="best so far")
         low = np.nanmin(value)
         size = abs(found.of_pd) or 1.0
         top = max(found.of_pd + 0.1 * size, low + 0.5 * size)

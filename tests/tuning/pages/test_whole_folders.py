@@ -23,7 +23,7 @@ from tuning.pages.contents import Contents, Written
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.search import Search
 from tuning.results.judged import Degraded, Judged
-from tuning.results.tuned import AGREEMENT, Robust
+from tuning.results.tuned import AGREEMENT, CHECKED, Robust
 
 
 def test_the_folder_of_evaluate(tmp_path):
@@ -58,7 +58,8 @@ def test_the_folder_of_a_search_over_an_ensemble(told):
     points = {
         "value": [0.9, 0.8, np.nan, 0.7, 0.75, 2.0], "penalty": [0.0, 0.1, np.inf, 0.0, 0.0, 0.0],
         "feasible": [True, False, False, True, True, True], "env_steps": np.arange(1, 7) * 1000,
-        "gradient_norm": [np.nan, 3.0, np.nan, 2.0, 1.0, np.nan] if told else [np.nan] * 6, "phase": ["population"] * 6,
+        "gradient_norm": [np.nan, 3.0, np.nan, 2.0, 1.0, np.nan] if told else [np.nan] * 6,
+        "phase": ["population"] * 4 + [CHECKED if told else "population"] * 2,
     }  # fmt: skip
     data = xr.Dataset({name: ("point", np.array(each)) for name, each in points.items()}, {"point": np.arange(count)})
     data["theta"] = (("point", "coordinate"), np.zeros((count, 2)))

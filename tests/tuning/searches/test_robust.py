@@ -368,7 +368,7 @@ def test_an_interrupted_search_goes_on_with_the_same_result(scenario, ensemble, 
     how, walked = {"method": "cmaes", "starts": 4, "iterations": 2}, []
     assert tuning.robust(scenario, ensemble, out=tmp_path, progress=stop(1), **how).interrupted
     resumed = tuning.robust(scenario, ensemble, out=tmp_path, progress=lambda now: walked.append(now.walked), **how)
-    assert walked == [False, True, True]
+    assert walked == [False, True, True, True]
     xr.testing.assert_equal(resumed.data, tuning.robust(scenario, ensemble, **how).data)
 
 
