@@ -7,6 +7,7 @@ kind and writes the shares; with a third argument, "claim" or "found", those of 
 import concurrent.futures
 import csv
 import functools
+import multiprocessing
 import os
 import sys
 from typing import NamedTuple
@@ -91,9 +92,14 @@ def false_claim(study, seed):
     return bool(real) or said.best is not None or "would better pd" in said.in_words
 
 
+def processes():
+    """Return a pool of new processes: JAX, which other tests have started, must not be forked."""
+    return concurrent.futures.ProcessPoolExecutor(PROCESSES, multiprocessing.get_context("spawn"))
+
+
 def false_claims(count, study):
     """Return in how many comparisons of laws that are alike anything is claimed."""
-    with concurrent.futures.ProcessPoolExecutor(PROCESSES) as pool:
+    with processes() as pool:
         return sum(pool.map(functools.partial(false_claim, study), range(count), chunksize=10))
 
 
@@ -105,7 +111,7 @@ def best_of(study, seed):
 
 def found(count, study):
     """Return in how many comparisons the law that is better is called so, and in how many another one is."""
-    with concurrent.futures.ProcessPoolExecutor(PROCESSES) as pool:
+    with processes() as pool:
         best = list(pool.map(functools.partial(best_of, study), range(count), chunksize=10))
     return best.count(LAWS[0]), sum(name in LAWS[1:] for name in best)
 
