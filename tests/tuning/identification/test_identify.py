@@ -342,7 +342,8 @@ def test_a_truth_that_the_model_does_not_have_is_never_a_narrow_wrong_answer(cha
     assert bool(told) == ("; the residuals refute the model in " in found.sentence)
     given = {key: each for key, each in found.estimates.items() if each.low is not None}
     wrong = [key for key, each in given.items() if not each.low < VALUES[key] < each.high]
-    assert not wrong or (told and width_of(found.fitted, found.problem, found.posterior).min() > 3)
+    widened = dict(zip(VALUES, width_of(found.fitted, found.problem, found.posterior), strict=False))
+    assert not wrong or (told and min(widened[key] for key in wrong) > 3)
 
 
 @pytest.mark.nightly
@@ -377,7 +378,8 @@ def test_rows_that_were_lost_with_their_commands_cost_only_what_they_hold():
     found = tuning.identify(SCENARIO, log, tuple(VALUES), starts=1)
     check_told(found)
     assert found.held_out["error_over_noise"] < 1.2
-    assert any(line.startswith("commands are missing in 14 holes") for line in found.warnings)
+    assert any(line.startswith("commands are missing in 12 holes") for line in found.warnings)
+    assert any(line.startswith("pauses: 2, 0.24 s in all") for line in found.warnings)  # where holes overlap
 
 
 @pytest.mark.nightly

@@ -149,7 +149,10 @@ def test_holes_of_the_commands_in_pauses_are_not_missing_and_stamps_of_rates_cou
         holes = np.stack([begins, begins + rng.uniform(0, 1, 4)], axis=1)
         off = rng.choice([-0.06, 0.06, 0.15], (2, 2))
         pauses = np.stack([holes[1:3, 0] + off[0], holes[1:3, 1] - off[1]], axis=1)
-        inside = [any(a > c - 0.1 and b < d + 0.1 for c, d in pauses) for a, b in holes]
+        holes = np.append(holes, [[20.0, 20.2], [20.23, 20.29]], axis=0)  # the second one lies beside the pause
+        pauses = np.append(pauses, [[19.99, 20.2]], axis=0)
+        inside = [any(c < b and a < d and a > c - 0.1 and b < d + 0.1 for c, d in pauses) for a, b in holes]
+        assert inside[-2:] == [True, False]
         seen = types.SimpleNamespace(unknown=holes, pauses=pauses)
         np.testing.assert_array_equal(Windows.missing.fget(seen), holes[~np.array(inside)])
         rows = types.SimpleNamespace(

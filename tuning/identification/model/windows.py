@@ -67,8 +67,8 @@ class Windows:
     @property
     def missing(self) -> Float[np.ndarray, "holes 2"]:
         """From when to when commands are missing, s, outside of pauses."""
-        begin, end = np.expand_dims(self.unknown.T, 2)
-        paused = (begin > self.pauses[:, 0] - _GAP) & (end < self.pauses[:, 1] + _GAP)
+        (begin, end), (start, stop) = np.expand_dims(self.unknown.T, 2), self.pauses.T
+        paused = (begin < stop) & (end > start) & (begin > start - _GAP) & (end < stop + _GAP)
         return np.asarray(self.unknown[~paused.any(axis=1)])
 
     @property
