@@ -365,10 +365,11 @@ def test_limits_are_judged_on_the_unseen_draw(scenario):
 
 @pytest.mark.slow
 def test_an_interrupted_search_goes_on_with_the_same_result(scenario, ensemble, tmp_path, stop):
-    how, walked = {"method": "cmaes", "starts": 4, "iterations": 2}, []
+    how, heard = {"method": "cmaes", "starts": 4, "iterations": 2}, []
     assert tuning.robust(scenario, ensemble, out=tmp_path, progress=stop(1), **how).interrupted
-    resumed = tuning.robust(scenario, ensemble, out=tmp_path, progress=lambda now: walked.append(now.walked), **how)
-    assert walked == [False, True, True, True]
+    resumed = tuning.robust(scenario, ensemble, out=tmp_path, progress=heard.append, **how)
+    assert [now.walked for now in heard] == [False, True, True, True]
+    assert [now.rounds_in_all for now in heard] == [3, 3, 4, 4]  # how many rounds a check takes is known when it begins
     xr.testing.assert_equal(resumed.data, tuning.robust(scenario, ensemble, **how).data)
 
 
