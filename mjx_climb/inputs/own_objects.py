@@ -139,8 +139,8 @@ def _with(found: Any, given: Mapping[str, Any], place: str, source: str) -> Comp
     except ConfigError as error:
         raise error.moved(key=f"{place}.{error.key}") from None
     changed = section.model_dump(exclude_unset=True)
-    changed |= {name: _array(changed[name]).astype(float) for name in made.VALUES if name in changed}
     try:
+        changed |= {name: _array(changed[name]).astype(float) for name in made.VALUES if name in changed}
         component: Component = found(**changed) if isinstance(found, type) else dataclasses.replace(found, **changed)
     except (TypeError, ValueError) as error:  # of its own checks
         raise ConfigError(source, place, reason=str(error).partition("\n")[0] or type(error).__name__) from None
