@@ -38,6 +38,7 @@ from tuning.problem.spaces import JOINT, to_gains64
 from tuning.results.tuned import CHECKED, Robust, Tuned, from_rounds, of_seeds
 
 FINALISTS = 8  # points at least that are checked, the scenario's own gains among them
+MOST = 32  # of them, where a GPU walks hundreds in a round: to find so many apart among all points takes seconds
 NEAR = 0.02  # root mean square difference, relative to the bounds' widths, below which two points are one finalist
 
 OwnMethod = str | Method | type[Method] | Callable[[Task], Points]  # a method, or the name of one
@@ -309,7 +310,7 @@ def finalists(
     ranked = theta[np.argsort(np.where(np.isfinite(merit), merit, np.inf), kind="stable")]
     ranked, chosen, size = ranked[(ranked != start).any(1)], [start], len(first.theta)
     rounds = math.ceil(FINALISTS / size)
-    while len(ranked) and len(chosen) < rounds * size:
+    while len(ranked) and len(chosen) < min(rounds * size, MOST):
         chosen.append(ranked[0])
         away = ((ranked - ranked[0]) / (space.upper - space.lower)) ** 2
         ranked = ranked[away.mean(1) > NEAR**2]

@@ -25,7 +25,7 @@ from tuning.problem.objectives import Limit, Objective, Term, objective
 from tuning.results import tuned
 from tuning.searches import tune
 from tuning.searches.shards import Rows
-from tuning.searches.tune import finalists
+from tuning.searches.tune import MOST, finalists
 
 FAST = ["duration=0.3"]
 SHORT_PUSHES = {"start": (0.05, 0.1), "length": (0.05, 0.1)}
@@ -272,6 +272,14 @@ def test_start_and_best_points_that_lie_apart_are_checked():
     assert [each.theta[:, 0].tolist() for each in asked] == [[0, 2, 1], [3, 0, 2], [1, 3, 0]]
     assert all(each.phase == tuned.CHECKED and each.directions is first.directions for each in asked)
     assert finalists(box(1, 0.4), first, evaluated, np.zeros(1))[0].theta[:, 0].tolist() == [0, 2, 2.01]
+
+
+def test_of_large_rounds_a_few_points_are_checked():
+    theta = np.arange(100.0)[:, None]
+    (asked,) = finalists(
+        box(1), Request(theta, None, ""), {"theta": theta, "value": theta[:, 0], "penalty": 0}, theta[0]
+    )
+    assert asked.theta[:, 0].tolist() == np.resize(np.arange(MOST), 100).tolist()
 
 
 def test_a_search_that_ends_with_one_point_a_round_checks_others_than_its_start():
